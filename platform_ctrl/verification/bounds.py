@@ -12,6 +12,7 @@ from scipy import optimize
 
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.system import System
 from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import changed, modes_of
 from platform_ctrl.design.loop import LoopOutcome, with_commands
@@ -124,9 +125,7 @@ def _plants_in(job: Job, outcome: LoopOutcome, inner: LoopOutcome | None, gain: 
         inside, K = _plants_in(job, inner, None), inner.closed.controller
         if inside is None:
             return None
-        controller = with_commands(inside, K)
-        raised = controller._replace(C=gain * controller.C, D=gain * controller.D)
-        return tracking_plants(job, outcome.spec, inner.spec, inside, raised)[0]
+        return tracking_plants(job, outcome.spec, inner.spec, inside, _times(gain, with_commands(inside, K)))[0]
     plants, made = outcome.closed.plants, plants_of(job, outcome.spec.read_by(outcome.spec.closed))
     if plants is None or made is None:
         return None
@@ -163,7 +162,11 @@ def _raised(
     """Return what the requirements are about, by default all of them, with the controller's gain times `gain`."""
     K = with_commands(plants, outcome.closed.controller)
     requirements = outcome.spec.requirements if requirements is None else requirements
-    return measure(plants, K._replace(C=gain * K.C, D=gain * K.D), requirements, exact=False)
+    return measure(plants, _times(gain, K), requirements, exact=False)
+
+
+def _times(gain: float, K: System) -> System:
+    return K._replace(C=gain * K.C, D=gain * K.D)
 
 
 def _ratios(metrics: LoopMetrics, requirements: Sequence[LoopRequirement]) -> list[float]:
@@ -181,18 +184,19 @@ def _risen(outcome: LoopOutcome, plants: PlantSet, near: float) -> tuple[float, 
     rising = [one for one, less, more in zip(every, before, after, strict=True) if more > less]
     measured = functools.partial(_raised, outcome, plants, requirements=rising)
 
-    def worst(gain: float) -> tuple[float, int]:
-        return max(((ratio, k) for k, ratio in enumerate(_ratios(measured(gain), rising))), default=(0.0, 0))
+    def worst(metrics: LoopMetrics) -> tuple[float, int]:
+        return max(((ratio, k) for k, ratio in enumerate(_ratios(metrics, rising))), default=(0.0, 0))
 
-    rise = _RANGE ** (1.0 / _STEPS if worst(near)[0] <= 1.0 else -1.0 / _STEPS)
+    rise = _RANGE ** (1.0 / _STEPS if worst(measured(near))[0] <= 1.0 else -1.0 / _STEPS)
     low = near
     for high in near * rise ** np.arange(1.0, _STEPS + 1.0):
-        if (worst(high)[0] > 1.0) != (rise < 1.0):
+        if (worst(measured(high))[0] > 1.0) != (rise < 1.0):
             break
         low = float(high)
     else:
         return None
     low, high = sorted((low, float(high)))
     # Where the loop is unstable nothing is measured: any ratio above 1 stands for it.
-    gain = float(optimize.brentq(lambda x: min(worst(x)[0], 2.0) - 1.0, low, high, xtol=_FOUND * low))
-    return gain, measured(gain).bandwidth, rising[worst(gain)[1]]
+    gain = float(optimize.brentq(lambda x: min(worst(measured(x))[0], 2.0) - 1.0, low, high, xtol=_FOUND * low))
+    end = measured(gain)
+    return gain, end.bandwidth, rising[worst(end)[1]]
